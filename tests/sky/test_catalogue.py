@@ -278,8 +278,12 @@ def test_rows_without_a_position_or_an_error_are_set_aside() -> None:
         assert records.set_aside.counts() == {"no error": 1, "no position": 2}
         assert list(records.rows) == [3]
     doubt = "3 of 4 rows lack a position or a positive error and are set aside"
-    remedy = "; fill_errors gives those with a position the typical error of their magnitude"
+    remedy = "; 1 error of 0 may be rounded, the least other is 0.1 arcsec: a sigma_floor=ARCSEC below that keeps them"
     assert f"{doubt}{remedy}" in source.doubts
+    table["sigma_arcsec"][2] = np.nan
+    remedy = "; fill_errors gives those with a position the typical error of their magnitude"
+    assert f"{doubt}{remedy}" in catalogue(table, epoch=2000).doubts
+    table["sigma_arcsec"][2] = 0.0
     assert len(catalogue(table, sigma_floor_arcsec=0.1).records()) == 2
 
 

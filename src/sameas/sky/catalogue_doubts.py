@@ -32,7 +32,7 @@ def doubts_of(
     Raises InputError: most right ascensions are beyond a turn, so that another unit or column is likelier.
     """
     lines = [
-        _error_doubt(astrometry, choice),
+        _error_doubt(table, astrometry, choice),
         _assumed_error_doubt(choice),
         _radians_doubt(astrometry, choice),
         _hours_doubt(astrometry, choice),
@@ -47,7 +47,7 @@ def doubts_of(
     return tuple(line for line in lines if line)
 
 
-def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _error_doubt(table: Table, astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.error.kind == "unknown":
         return ""
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
@@ -67,6 +67,13 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
             return text
+        zero = placed & bool(choice.error.columns)
+        for column in choice.error.columns:
+            zero &= np.ma.filled(table[column.name] == 0.0, False)
+        if zero.any():
+            # Rounded to the digits of the column, as those of the brightest sources.
+            text += f"; {counted(np.count_nonzero(zero), 'error')} of 0 may be rounded, the least other is "
+            return Message(f"{text}{known.min():.2g} arcsec: ", naming("a {sigma_floor:ARCSEC} below that keeps them"))
         remedy = naming("{fill_errors} gives those with a position the typical error of their magnitude")
         return Message(f"{text}; ", remedy)
     return ""
