@@ -25,7 +25,7 @@ from sameas.many.observations import Joint, Source, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms, pairs_of
 from sameas.many.sets import Sets
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.result import probability_text
 
 #: Least probability of a listed rival (chosen).
@@ -437,7 +437,7 @@ def _lines(x: ObjectExplanation) -> list[str]:
     summed = "summed over all partitions" if x.exact else "approximate, improbable sets left out"
     lines = [
         f"Object {x.number} is {chosen}, probability {probability_text(chosen.probability)}.",
-        f"Group {x.group}: {x.records} records; probabilities are {summed}.",
+        f"Group {x.group}: {counted(x.records, 'record')}; probabilities are {summed}.",
         "",
     ]
     first = x.rivals[:MAX_RIVALS]
