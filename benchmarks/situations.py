@@ -1,8 +1,8 @@
 """Thirteen situations at sea and in the air, as files and through the live watch: stated probabilities against truth.
 
 Each situation is written in formats of the field with sensor files that give kinds and sites only, and goes through
-what ``sameas picture`` and, with ``--live``, ``sameas watch`` do. Scored, as in ``hard``, is every object with two
-records or an alternative, every 10 s after two minutes: right, if its records are of one real object and no other
+what ``sameas picture`` and, with ``--live``, ``sameas watch`` do. Scored is every object with two records, an
+alternative, or a part of it elsewhere, every 10 s after two minutes: right, if its records are of one real object and no other
 source shows that one elsewhere; wrong, if they are of two, or with a false echo; else split. An echo of two objects
 that the radar does not resolve is of either. *Numbers* counts how often real objects change the object number.
 """
@@ -55,7 +55,7 @@ class Score:
         p, rival = (np.ma.filled(objects[name], np.nan) for name in ("probability", "p_runner_up"))
         for row, n in enumerate(objects["object"].tolist()):
             own = members.get(n, [])
-            if not own or (len(own) < 2 and not rival[row] > 0.0):
+            if not own:
                 continue
             common = frozenset.intersection(*(of[k] for k in own)) or (frozenset([-1]) if len(own) == 1 else None)
             if common is None:
@@ -63,7 +63,8 @@ class Score:
                 continue
             inside = {sources[k] for k in own}
             elsewhere = [any(s not in inside and m != n for s, m in alone.get(k, ())) for k in common]
-            self._append(p[row], right=not all(elsewhere), wrong=False)
+            if len(own) > 1 or rival[row] > 0.0 or all(elsewhere):
+                self._append(p[row], right=not all(elsewhere), wrong=False)
         self._count_changes(alone)
 
     def _append(self, p: float, right: bool, wrong: bool) -> None:

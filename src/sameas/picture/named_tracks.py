@@ -14,7 +14,8 @@ prediction of the previous one measures e: ν = e′ − e = (G − 1) e + (B′
 covariance of (e, z) by all reports of the track; :func:`sameas.picture.error_factors.error_update` is one step.
 
 A report farther from its prediction than one correct report in 10⁹ restarts the track without history: its id went to
-another object, or the object moved in a way that its motion model excludes.
+another object. An object that transmits its own id keeps it, and moved in a way that its motion model excludes, as a
+glider that circles: the growth is then as large as the residual (:meth:`NewReports.unmodelled_motion`).
 
 Source: METHOD 1; autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
 """
@@ -30,7 +31,7 @@ import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, ColumnTable, FloatArray, IntArray, numbers_of, taken, taken_plane
 from sameas.gate import ChiSquare
-from sameas.gaussian import log_determinant
+from sameas.gaussian import log_determinant, mahalanobis_sq
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.kernels.tracks import places_of
 from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ, ErrorCorrelation, growth
@@ -342,6 +343,8 @@ class NamedTracks:
             shift=taken(shift, k), motion=taken(motion, k), root_last=taken(root_last, k), root=taken(root, k),
         )  # fmt: skip
         correlation = reports.correlation_after(self.error_correlation)
+        unmodelled = reports.unmodelled_motion(old[k] + new[k])
+        old[k], drift[k] = old[k] + unmodelled, drift[k] + unmodelled
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
         innovation_model(root_last, root, old, new, share, decaying, slope, noise)
@@ -365,10 +368,15 @@ class NamedTracks:
             new_report=new_report, log_kept=log_kept, log_own=log_own, error_mean=updated_mean,
             error_covariance=updated_covariance, instant_s=scan.now.instant_s, reports=reports,
         )  # fmt: skip
-        consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - NEW_TRACK_PROBABILITY).limit(2))
+        consistent = ~new_report | (chi_sq <= _new_track_chi_sq())
         if consistent.all():
             return step, correlation
         return replace(step.take(np.flatnonzero(consistent)), restarted=number[~consistent]), correlation
+
+
+def _new_track_chi_sq() -> float:
+    """χ² of a residual beyond which a report is of another object."""
+    return ChiSquare(1.0 - NEW_TRACK_PROBABILITY).limit(2)
 
 
 @dataclass(frozen=True)
@@ -424,6 +432,22 @@ class NewReports:
     def _common(self, which: IntArray) -> FloatArray:
         """L L′ᵀ: the covariance of two reports with fully correlated errors."""
         return np.asarray(taken(self.root_last, which) @ taken(self.root, which).transpose(0, 2, 1))
+
+    def unmodelled_motion(self, covariance: FloatArray) -> FloatArray:
+        """(k, 2, 2) the covariance, beside that of the motion model, of the predictions of objects that transmit their
+        own ids, can have moved so far, and moved in a way that the model excludes; 0 of all others.
+
+        covariance : (k, 2, 2) of ν, if the errors of two reports were independent.
+
+        So a circling glider's prediction tells little of her place, and what is known of her and of other tracks stays:
+        begun anew every ten seconds, gliders in one thermal were paired by each instant alone.
+        """
+        names_itself = np.array([KINDS[one.kind].self_named for one in self.scan.now.descriptions], bool)
+        excluded = mahalanobis_sq(self.shift, covariance) > _new_track_chi_sq()
+        excluded &= names_itself[self.scan.source[self.place]]
+        moved_sq = np.sum(self.shift**2, axis=1)
+        excluded &= moved_sq <= (JUMP_SPEEDS * self.scan.speed_m_per_s[self.place] * self.elapsed + JUMP_M) ** 2
+        return np.asarray(np.where(excluded, 0.5 * moved_sq, 0.0)[:, None, None] * np.eye(2))
 
     def _motions(self, which: IntArray) -> tuple[FloatArray, FloatArray]:
         """D, and the part of it that comes from errors of measured velocities."""
