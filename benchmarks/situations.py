@@ -2,9 +2,9 @@
 
 Each situation is written in formats of the field with sensor files that give kinds and sites only, and goes through
 what ``sameas picture`` and, with ``--live``, ``sameas watch`` do. Scored is every object with two records, an
-alternative, or a part of it elsewhere, every 10 s after two minutes: right, if its records are of one real object and no other
-source shows that one elsewhere; wrong, if they are of two, or with a false echo; else split. An echo of two objects
-that the radar does not resolve is of either. *Numbers* counts how often real objects change the object number.
+alternative, or a part of it elsewhere, every 10 s after two minutes: right, if its records are of one real object and
+no other source shows that one elsewhere; wrong, if they are of two, or with a false echo; else split. An echo of two
+objects that the radar does not resolve is of either. *Numbers* counts how often real objects change the object number.
 """
 
 from __future__ import annotations
