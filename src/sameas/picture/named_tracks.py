@@ -53,6 +53,10 @@ JUMP_SPEEDS, JUMP_M = 3.0, 300.0
 #: Share of their ways by which those of two tracks of one object may differ, by a radar's gain, turn or late stamps.
 WAY_SHARE = 0.1
 
+#: Time without a report after which a track that its motion model excludes begins anew, whoever names it (chosen): the
+#: reports of an aircraft in a turn are then of her and of a radar's track alike, which looked like evidence for two.
+GAP_S = 15.0
+
 NEW_TRACK_PROBABILITY = 1e-9  # a track restarts beyond the χ² limit that this share of correct reports exceeds
 
 
@@ -440,11 +444,12 @@ class NewReports:
         covariance : (k, 2, 2) of ν, if the errors of two reports were independent.
 
         So a circling glider's prediction tells little of her place, and what is known of her and of other tracks stays:
-        begun anew every ten seconds, gliders in one thermal were paired by each instant alone.
+        begun anew every ten seconds, gliders in one thermal were paired by each instant alone. After a gap nothing is
+        known that would be worth keeping.
         """
         names_itself = np.array([KINDS[one.kind].self_named for one in self.scan.now.descriptions], bool)
         excluded = mahalanobis_sq(self.shift, covariance) > _new_track_chi_sq()
-        excluded &= names_itself[self.scan.source[self.place]]
+        excluded &= names_itself[self.scan.source[self.place]] & (self.elapsed <= GAP_S)
         moved_sq = np.sum(self.shift**2, axis=1)
         excluded &= moved_sq <= (JUMP_SPEEDS * self.scan.speed_m_per_s[self.place] * self.elapsed + JUMP_M) ** 2
         return np.asarray(np.where(excluded, 0.5 * moved_sq, 0.0)[:, None, None] * np.eye(2))
