@@ -1,7 +1,8 @@
 """Pictures of dense traffic: stated probabilities against the truth.
 
-Ships side by side in a lock, pilot boats alongside, tugs and their tows, ferries across a fairway, aircraft above each
-other in a stack. Scored as the scenes of ``hard``; none was used to choose a number of the library.
+Ships side by side in a lock, pilot boats alongside, tugs and their tows, ferries across a fairway, boats in tight
+turns, aircraft above each other in a stack. Scored as the scenes of ``hard``; none was used to choose a number of the
+library.
 """
 
 from __future__ import annotations
@@ -124,6 +125,17 @@ def stack(rng: np.random.Generator) -> Paths:
     return Paths(position + 5000.0, 2000.0 + 300.0 * np.arange(8))
 
 
+def agile(rng: np.random.Generator) -> Paths:
+    """Twelve rigid-hulled boats at 12 m/s; every eight seconds half of them begin a turn of some 17° a second."""
+    boats, parts = [], len(TIME_S) // 8 + 1
+    for _ in range(12):
+        turn = np.repeat(rng.normal(0.0, 0.3, parts) * (rng.random(parts) < 0.5), 8)[: len(TIME_S)]
+        heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(turn)
+        way = np.cumsum(12.0 * np.column_stack([np.sin(heading), np.cos(heading)]), axis=0)
+        boats.append(rng.uniform(300.0, 1200.0, 2) + way)
+    return Paths.of(*boats)
+
+
 def _of(paths: Callable[[np.random.Generator], Paths]) -> Callable[..., Paths]:
     return lambda _, rng: paths(rng)
 
@@ -161,6 +173,9 @@ KINDS = (
     _kind("ferries, AIS 2 s late", (replace(AIS, late_s=2.0), *FAR[1:]), fairway),
     _kind("ferries, radar with 2 % of range, clutter", (AIS, replace(RADAR, range_share=0.02, false=6.0)), fairway),
     _kind("ferries, AIS and trackers with gaps", tuple(replace(one, gap_s=45.0) for one in FAR), fairway),
+    _kind("boats in tight turns, trackers of 8 m", NEAR, agile),
+    _kind("boats in tight turns, AIS every 3 s, a tracker of 15 m", (replace(NEAR[0], period_s=3.0),
+          Sensor("west", sigma_m=15.0)), agile),
     _kind("aircraft in a stack, heights in most records", (ADS_B, AIR_RADAR), stack, width_m=10000.0),
     _kind("aircraft in a stack, no heights of the radar", (ADS_B, replace(AIR_RADAR, heights=0.0)), stack,
           width_m=10000.0),

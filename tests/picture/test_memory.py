@@ -627,19 +627,26 @@ def test_an_offset_that_is_subtracted_is_no_way_of_any_track():
     assert (watch.displaced().memory.tracks.log_met(boat, turbines, 1e-6) == 0.0).all()
 
 
-@pytest.mark.parametrize(("kind", "jump_m", "restarts"), [
-    ("ads-b", 0.0, False), ("ads-b", 2e4, True), ("tracks", 0.0, True),
+@pytest.mark.parametrize(("kind", "beside", "jump_m", "restarts"), [
+    ("ads-b", None, 0.0, False), ("ads-b", None, 2e4, True), ("ads-b", "tracks", 0.0, True), ("ais", None, 0.0, True),
+    ("tracks", None, 0.0, True),
 ])  # fmt: skip
-def test_an_aircraft_that_circles_is_not_another_one_if_it_names_itself(kind, jump_m, restarts):
+def test_an_aircraft_that_circles_is_not_another_one_where_all_name_themselves(kind, beside, jump_m, restarts):
     """No motion model predicts a glider in a thermal: her track began anew at each step of the memory, and gliders of
-    two sources were paired by each instant alone. A radar's number may have gone to another object."""
+    two sources were paired by each instant alone. A radar's track begins anew by the same motion, and a history that
+    only the other one kept was evidence for two: boats with AIS in tight turns were two in one of two instants."""
     rng, times = np.random.default_rng(4), np.arange(0.0, 60.0, 10.0)
     angle = 0.2 * times
     x = 200.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[None]
     v = 40.0 * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)[None]
     x[:, 4:] += [jump_m, 0.0]
-    described = replace(describe("one", kind, 4.0), motion=Motion(4.0, 150.0))
-    scene, tracks, restarted = Scene.of([feed(rng, described, times, x, v, 10.0, ["a"])]), NamedTracks(), []
+    sources = [
+        replace(describe(name, one, 4.0), motion=Motion(4.0, 150.0))
+        for name, one in (("one", kind), ("two", beside))
+        if one
+    ]
+    scene = Scene.of([feed(rng, described, times, x, v, 10.0, ["a"]) for described in sources])
+    tracks, restarted = NamedTracks(), []
     for time_s in times:
         tracks, step = tracks.advance(Scan.of(scene.at(time_s), Tuning()))
         restarted.append(len(step.restarted) > 0)

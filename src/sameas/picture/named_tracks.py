@@ -14,8 +14,9 @@ prediction of the previous one measures e: ν = e′ − e = (G − 1) e + (B′
 covariance of (e, z) by all reports of the track; :func:`sameas.picture.error_factors.error_update` is one step.
 
 A report farther from its prediction than one correct report in 10⁹ restarts the track without history: its id went to
-another object. An object that transmits its own id keeps it, and moved in a way that its motion model excludes, as a
-glider that circles: the growth is then as large as the residual (:meth:`NewReports.unmodelled_motion`).
+another object, or the object moved in a way that its motion model excludes. Where all tracks are of aircraft that
+transmit their own ids, it is the latter: the growth is then as large as the residual
+(:meth:`NewReports.unmodelled_motion`).
 
 Source: METHOD 1; autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
 """
@@ -52,10 +53,6 @@ MARK_AGE_S = 30.0
 JUMP_SPEEDS, JUMP_M = 3.0, 300.0
 #: Share of their ways by which those of two tracks of one object may differ, by a radar's gain, turn or late stamps.
 WAY_SHARE = 0.1
-
-#: Time without a report after which a track that its motion model excludes begins anew, whoever names it (chosen): the
-#: reports of an aircraft in a turn are then of her and of a radar's track alike, which looked like evidence for two.
-GAP_S = 15.0
 
 NEW_TRACK_PROBABILITY = 1e-9  # a track restarts beyond the χ² limit that this share of correct reports exceeds
 
@@ -438,18 +435,20 @@ class NewReports:
         return np.asarray(taken(self.root_last, which) @ taken(self.root, which).transpose(0, 2, 1))
 
     def unmodelled_motion(self, covariance: FloatArray) -> FloatArray:
-        """(k, 2, 2) the covariance, beside that of the motion model, of the predictions of objects that transmit their
-        own ids, can have moved so far, and moved in a way that the model excludes; 0 of all others.
+        """(k, 2, 2) the covariance, beside that of the motion model, of the predictions of aircraft that can have moved
+        so far, and moved in a way that the model excludes; 0 of all others.
 
         covariance : (k, 2, 2) of ν, if the errors of two reports were independent.
 
         So a circling glider's prediction tells little of her place, and what is known of her and of other tracks stays:
-        begun anew every ten seconds, gliders in one thermal were paired by each instant alone. After a gap nothing is
-        known that would be worth keeping.
+        begun anew every ten seconds, gliders in one thermal were paired by each instant alone. Only where all sources
+        are of aircraft that transmit their own ids: the tracks of a radar begin anew by the same motion, and what one
+        of two tracks of one object keeps would then be evidence for two.
         """
-        names_itself = np.array([KINDS[one.kind].self_named for one in self.scan.now.descriptions], bool)
+        kinds = [KINDS[one.kind] for one in self.scan.now.descriptions]
+        if not all(kind.self_named and kind.target == "aircraft" for kind in kinds):
+            return np.zeros((len(self.shift), 2, 2))
         excluded = mahalanobis_sq(self.shift, covariance) > _new_track_chi_sq()
-        excluded &= names_itself[self.scan.source[self.place]] & (self.elapsed <= GAP_S)
         moved_sq = np.sum(self.shift**2, axis=1)
         excluded &= moved_sq <= (JUMP_SPEEDS * self.scan.speed_m_per_s[self.place] * self.elapsed + JUMP_M) ** 2
         return np.asarray(np.where(excluded, 0.5 * moved_sq, 0.0)[:, None, None] * np.eye(2))
