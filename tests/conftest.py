@@ -1,4 +1,5 @@
-"""Before a run: delete kernels compiled from older sources. At collection: the marker ``slow_after``."""
+"""Before a run: delete kernels compiled from older sources. At collection: the markers ``slow_after`` and
+``long_after``."""
 
 from collections import Counter
 from pathlib import Path
@@ -22,12 +23,14 @@ def pytest_configure(config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """``slow_after(n)`` marks all cases of a test after the first n as ``slow``, before ``-m`` selects."""
+    """``slow_after(n)`` marks all cases of a test after the first n as ``slow``, ``long_after(n)`` as ``long``, before
+    ``-m`` selects."""
     cases = Counter()
     for item in items:
-        marker = item.get_closest_marker("slow_after")
-        if marker is not None:
-            test = item.nodeid.partition("[")[0]
-            cases[test] += 1
-            if cases[test] > marker.args[0]:
-                item.add_marker("slow")
+        for mark in ("slow", "long"):
+            marker = item.get_closest_marker(f"{mark}_after")
+            if marker is not None:
+                test = mark, item.nodeid.partition("[")[0]
+                cases[test] += 1
+                if cases[test] > marker.args[0]:
+                    item.add_marker(mark)

@@ -188,6 +188,7 @@ def test_em_iterations_may_reach_their_limit_before_and_after_the_gate_widens(li
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_unrelated_sources_learn_nothing_from_magnitudes():
     rng = np.random.default_rng(6)
     first, second = (Records.of(rng.uniform(0.0, 40.0, (1000, 2)), sigma=0.3) for _ in range(2))

@@ -62,6 +62,7 @@ def test_the_learned_curve_is_the_ratio_of_the_true_densities(found):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_numbers_of_partners_and_of_false_matches_are_as_expected():
     """No pair supports itself: local densities and column evidence exclude its own records."""
     too_many, wrong, expected, variance = [], 0, 0.0, 0.0

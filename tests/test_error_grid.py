@@ -228,6 +228,7 @@ def test_a_tail_of_few_pairs_is_found_and_its_absence_too():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tail", [(0.0, 1.0), (0.15, 4.0)])
+@pytest.mark.long_after(1)
 def test_doubtful_pairs_are_as_probable_as_stated_with_and_without_a_tail(tail):
     scenes = [
         formal_field(np.random.default_rng([22, k]), 60, tail=tail, quoted_arcsec=(0.05, 0.5), per_deg2=1_400_000.0)

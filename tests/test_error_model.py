@@ -39,6 +39,7 @@ def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factors, floor", [((1.0, 1.0), 0.0), ((1.7, 1.0), 0.0), ((1.0, 1.5), 0.1), ((0.7, 2.0), 0.0)])
+@pytest.mark.long_after(1)
 def test_factors_and_floor_are_recovered_within_their_errors(factors, floor):
     found = [error_model(answer([1, k], factors=factors, floor=floor)) for k in range(8)]
     for name, true in (("factor_1", factors[0]), ("factor_2", factors[1])):
@@ -246,6 +247,7 @@ def test_errors_all_wrong_by_one_factor_have_no_tail(quoted):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_share_of_the_tail_is_found_within_its_standard_error():
     tails = [estimated_tail(seed, share=0.04, times=6.0) for seed in range(20)]
     pull = np.array([(one.share.value - 0.04) / one.share.standard_error for one in tails])

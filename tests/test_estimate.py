@@ -75,6 +75,7 @@ def test_standard_errors_of_all_estimates_cover_the_truth():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 1.4])
+@pytest.mark.long_after(1)
 def test_the_number_of_common_objects_has_its_stated_error_where_errors_and_shares_are_uncertain_together(factor):
     """Ellipses of 3 to 8 arcsec with many candidates. The stated error was 1.4 times too small: that of the scale was
     left out, and iterations ended while scale and share still moved in opposite directions."""
@@ -118,6 +119,7 @@ def test_given_densities_are_used_and_shares_still_estimated():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_common_objects_in_crowds_are_not_underestimated_by_the_error_of_messages():
     """Messages give too few pairs, and the shares estimated from them multiplied that: 2 % were missing."""
     expected = true = 0.0

@@ -94,6 +94,7 @@ def test_covariance_intersection_is_consistent_for_any_correlation():
 
 
 @pytest.mark.parametrize("k", [2, 3, 5])
+@pytest.mark.long_after(1)
 def test_weights_of_a_covariance_intersection_are_optimal(k):
     rng = np.random.default_rng(8)
     p = covariances(rng, 200, k, d=4)

@@ -232,6 +232,7 @@ def faint_objects(rng, n):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_chance_pairs_of_rare_grades_do_not_support_each_other():
     """Of sources whose errors are strongly correlated too many pairs were wrong, by 3.8 standard deviations."""
     mistaken, expected, variance = 0, 0.0, 0.0

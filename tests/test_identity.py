@@ -163,6 +163,7 @@ def test_records_without_identity_are_matched_by_position_only():
         assert len(pairs) and not rule(pairs).log_ratio.any()
 
 
+@pytest.mark.long
 def test_identity_decides_pairs_that_positions_leave_open():
     prior, field = CommonObjects(0.3, 0.3), Field(1e-4)
     one, two, agreeing = scene((["4B1814", "3C6444"], ["4B1814", "3C6444"]), apart=45.0)

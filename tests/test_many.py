@@ -325,6 +325,7 @@ def test_groups_too_large_for_a_sum_under_a_count_prior_use_branch_and_bound():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_omitted_sets_are_reported_as_a_gap():
     rng = np.random.default_rng(24)
     sources = field_scene(rng, 4, 8, extent=6.0)

@@ -45,6 +45,7 @@ def test_sets_near_a_partition_give_the_answer_of_all_sets(n_sources, seed):
     assert missing < 1e-3
 
 
+@pytest.mark.long
 def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects():
     """Formerly 452 objects were found where there were 100, and none of them was right."""
     right, stated = 0, 0.0
@@ -61,6 +62,7 @@ def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects(
 
 
 @pytest.mark.parametrize("close", [0.05, pytest.param(0.2, marks=pytest.mark.long)])
+@pytest.mark.long_after(1)
 def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one(close):
     """Merging clusters alone ends with two objects of many records in three clusters, e⁷⁰ times less probable."""
     sources, objects, _ = scene(np.random.default_rng(3), 20, 30, close, MISSED)
@@ -68,6 +70,7 @@ def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one
     assert value(found) >= true_value(found, objects) - 1e-6
 
 
+@pytest.mark.long
 def test_objects_that_sit_in_fewer_clusters_are_divided():
     """Merging and assigning alone end with the twelve objects in eleven clusters, e³⁷ times less probable."""
     sources, objects, _ = scene(np.random.default_rng(0), 20, 12, 0.4, MISSED)
@@ -95,6 +98,7 @@ def true_value(found: Objects, objects: list[np.ndarray]) -> float:
     return float(sum(terms.linear_of(one)[0] + records.log_joint(one)[0] for one in several))
 
 
+@pytest.mark.long
 def test_the_order_of_many_sources_changes_nothing():
     rng = np.random.default_rng(5)
     sources, _, _ = scene(rng, 10, 30, 0.05, MISSED)

@@ -214,6 +214,7 @@ def test_indistinguishable_objects_are_not_certain(n):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_crowd_with_too_many_sets_is_not_declared_single():
     """Any floor that keeps few enough sets keeps none, and every record would be single with certainty."""
     rng = np.random.default_rng(0)

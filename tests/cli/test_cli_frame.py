@@ -240,6 +240,7 @@ def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("scale", "times"), [(1.0, "2"), (8.0, "0.25"), (2.0 * 0.63, "1.6")])
+@pytest.mark.long_after(1)
 def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, sameas, tmp_path, scale, times):
     """Binned pixels and reducers of the focal length were refused."""
     where = {"SECPIX": scale, "RA": WHERE[0], "DEC": WHERE[1]}

@@ -127,6 +127,7 @@ MOORED, AT_ANCHOR = 5, 1
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("radar", "says_so"), [(False, False), (True, False), (False, True)])
+@pytest.mark.long_after(1)
 def test_a_departure_along_berthed_ships_raises_no_alarms_of_them(radar, says_so):
     ships = berthed(np.random.default_rng(5))
     alarms = Sea(DEPARTURE, ships, status=dict.fromkeys(ships, MOORED) if says_so else {}, radar=radar).run(

@@ -384,6 +384,7 @@ def test_a_recording_is_replayed_as_it_was_received(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_replay_as_received_waits_for_the_picture_and_ends_with_the_recording(tmp_path, sensors):
     path, _ = sensors
     names = [RecordedSource("ais", "ais"), RecordedSource("radar", "marine radar")]

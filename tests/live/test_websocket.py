@@ -256,6 +256,7 @@ POST, GET = "POST /signalk/v1/access/requests HTTP/1.1", "GET /signalk/v1/reques
 @pytest.mark.parametrize(
     "granted", [{"state": "COMPLETED", "accessRequest": GRANTED}, {"state": "COMPLETED"} | GRANTED]
 )
+@pytest.mark.long_after(1)
 def test_access_is_requested_once_and_the_token_kept_for_its_owner(tmp_path, granted):
     file = tmp_path / "access.json"
     server, login = Guarded([PENDING, PENDING, ("200 OK", granted)]), Login(access_file=file)

@@ -78,6 +78,7 @@ def test_three_direction_finders_show_each_emitter_once_and_no_ghost():
     assert sorted(emitter.tolist()) == [0, 1, 2] and distance_m.max() < 400.0
 
 
+@pytest.mark.long
 def test_two_direction_finders_find_one_emitter_also_if_they_take_turns():
     for delay_s in (0.2, 2.5):
         distance_m, emitter = places_shown(direction_finders(2, 1, delay_s))
@@ -93,6 +94,7 @@ def nees(apart_m: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.einsum("kv,kvw,kw->k", apart_m, np.linalg.inv(covariance), apart_m) / 2.0
 
 
+@pytest.mark.long
 def test_offsets_of_direction_finders_show_where_three_of_them_cross():
     true = (1.5, -2.0, 1.0)
     scene, biases = direction_finders(3, 3, frequencies=True, offset_deg=true).registered()

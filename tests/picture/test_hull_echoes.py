@@ -48,6 +48,7 @@ def confirmed_at(scene, along, across, reach=(160.0, 60.0)):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("echoes", [1.0, 3.0])
+@pytest.mark.long_after(1)
 def test_a_hull_of_several_plots_a_scan_is_one_object(echoes):
     """With two plots a scan it was two for most of the time, with four 1.6."""
     assert np.mean([confirmed_at(ferry_scene(seed, echoes), 0.0, 0.0) for seed in range(2)]) < 1.2
@@ -55,6 +56,7 @@ def test_a_hull_of_several_plots_a_scan_is_one_object(echoes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("echoes", [0.0, 1.0])
+@pytest.mark.long_after(1)
 def test_a_boat_beside_a_hull_is_an_object(echoes):
     found = [confirmed_at(ferry_scene(seed, echoes, (0.0, 110.0)), 0.0, 110.0, (50.0, 50.0)) for seed in range(2)]
     assert np.mean(found) > 0.9

@@ -117,6 +117,7 @@ def changes(picture):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_common_echo_of_two_vessels_does_not_alternate():
     steady = restless = 0
     for seed in range(3):

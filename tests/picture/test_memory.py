@@ -415,6 +415,7 @@ def test_tracks_that_begin_between_two_steps_of_the_memory_keep_their_numbers():
     assert all(len(found) == 1 for found in numbers.values()), numbers
 
 
+@pytest.mark.long
 def test_tracks_that_begin_and_end_between_two_steps_of_the_memory_are_forgotten():
     """A false track of six seconds, every 20 s another: their ids time out, and they count as short tracks."""
     rng, times = np.random.default_rng(1), np.arange(0.0, 241.0, 1.0)

@@ -142,6 +142,7 @@ def test_an_identified_object_that_returns_gets_its_old_number(hours, kept_h, sa
     assert o["stage"][mine][-1] == "confirmed"
 
 
+@pytest.mark.long
 def test_ids_that_stay_away_are_forgotten_and_with_them_their_history():
     """Every MMSI ever seen was kept: the memory of a watch of weeks grew, and its ticks became slower."""
     rng, times = np.random.default_rng(1), np.arange(0.0, 2001.0, 20.0)

@@ -80,6 +80,7 @@ def confirmed_of(scene, motion, every_s=5.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("p_detected", "clutter"), [(0.8, 40.0), (0.35, 10.0)])
+@pytest.mark.long_after(1)
 def test_boats_without_names_are_found_in_clutter_and_clutter_is_not_confirmed(p_detected, clutter):
     """Any three scans of five confirmed an object: in dense clutter most were false, and weak boats were none."""
     found, numbers, false, real = [], [], 0, 0
@@ -93,6 +94,7 @@ def test_boats_without_names_are_found_in_clutter_and_clutter_is_not_confirmed(p
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_scans_between_two_instants_are_used():
     """At every 20 s, seven of eight scans were lost: boats that a scan shows with 35 % were confirmed for 17 % of the
     time."""
@@ -183,6 +185,7 @@ def test_the_share_of_objects_not_seen_before():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_is_assumed_is_counted_and_a_shore_is_not_boats():
     """Radar described by its kind only, which misses two of three ships, with forty echoes of a shore in each scan:
     each stretch of the shore was an object."""

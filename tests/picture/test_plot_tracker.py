@@ -482,6 +482,7 @@ def test_object_tables_can_be_split_and_joined():
 
 
 @pytest.mark.slow_after(1)
+@pytest.mark.long
 def test_two_that_a_radar_shows_as_one_stay_two_while_a_lidar_sees_both_at_times():
     """Two boats 15 m apart, 150 m from a radar that has the echo of one only, and from a lidar that misses each in 60 %
     of its scans: with the radar's resolution described, the other is not ended by echoes that it cannot have."""

@@ -44,6 +44,7 @@ def robust(values):
     [(GaussianProfile(3.0), None), (Moffat(3.0), None), (Moffat(1.5), None), (Moffat(2.5), Trail(8.0, 30.0))],
     ids=["gaussian", "moffat", "undersampled", "trailed"],
 )
+@pytest.mark.long_after(1)
 def test_normalised_errors_have_unit_variance(psf, trail):
     errors, snr, flux = [], [], []
     for seed in range(2):

@@ -189,6 +189,7 @@ def test_normalised_residuals_have_unit_variance(found: FrameIdentification) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_magnitudes_distinguish_neighbours_in_a_crowd() -> None:
     crowd = scene(3, stars=30_000, false=4_000)
     header = ApproximateWcs(crowd.pointing.to_wcs((SIDE, SIDE)))

@@ -456,6 +456,7 @@ def test_rare_combinations_have_the_density_of_one_share_everywhere() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ten_catalogues_of_different_depths() -> None:
     rng = np.random.default_rng(6)
     ra, dec, brightness = rng.uniform(10.0, 10.1, 300), rng.uniform(-0.05, 0.05, 300), rng.uniform(0.0, 1.0, 300)

@@ -398,6 +398,7 @@ def with_movers(seed, rates, fluxes, *, count=8):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_probabilities_of_injected_movers_are_calibrated():
     rng = np.random.default_rng(5)
     p, right, seen, got, n = [], [], 0, 0, 12

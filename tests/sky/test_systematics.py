@@ -64,6 +64,7 @@ def test_the_rotation_is_found_within_its_errors(area, n, vector):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_standard_errors_are_those_of_repeated_trials():
     area, vector = Cap(200.0, 30.0, 0.3), np.array([4.0, -3.0, 0.0])
     pulls = []

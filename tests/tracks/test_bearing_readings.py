@@ -71,6 +71,7 @@ def test_wrong_bearings_establish_no_offset(reading, ids):
 
 @pytest.mark.slow
 @READINGS
+@pytest.mark.long_after(1)
 def test_wrong_bearings_of_a_boats_radar_establish_no_offset_and_are_doubted(reading):
     misread = 0
     for seed in range(2):
@@ -82,6 +83,7 @@ def test_wrong_bearings_of_a_boats_radar_establish_no_offset_and_are_doubted(rea
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ids", [False, True])
+@pytest.mark.long_after(1)
 def test_offsets_of_a_radar_that_is_read_rightly_stay_established(ids):
     right = 0
     for seed in range(8):

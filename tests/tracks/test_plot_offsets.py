@@ -195,6 +195,7 @@ def test_two_search_peaks_with_one_solution_are_not_ambiguous():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_echoes_of_the_shore_beside_a_berth_are_not_surely_the_ship_there():
     """The radar sees a ship in one scan of five, and the quay beside her as often; both were assumed otherwise."""
     sure = wrong = 0
