@@ -190,6 +190,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width, prior", [(6, "PerPair(0.0)"), (2, "CommonObjects(0.2, 0.1)")])
+@pytest.mark.long_after(1)
 def test_memory_of_a_group_of_5000_records_grows_with_its_candidates_only(width, prior):
     program = THOUSANDS.format(n=5000, width=width, prior=prior)
     # The small group loads the compiler first, so that its memory does not count.

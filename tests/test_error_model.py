@@ -55,6 +55,7 @@ def test_factors_and_floor_are_recovered_within_their_errors(factors, floor):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_without_a_floor_the_fitted_floor_is_within_its_error_of_zero():
     floors = [error_model(answer([6, k])).floor for k in range(20)]
     beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
@@ -62,6 +63,7 @@ def test_without_a_floor_the_fitted_floor_is_within_its_error_of_zero():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_displaced_records_do_not_bias_floor_and_factor():
     found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(8)]
     for name, true in (("factor_1", 1.7), ("factor_2", 1.0)):

@@ -54,6 +54,7 @@ def test_probabilities_with_grades_are_calibrated(frames, found):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_number_of_common_objects_is_not_biased(frames, found):
     more = [exposure(np.random.default_rng([12, k]), side_deg=0.12) for k in range(24)]
     estimates = [estimate for _, estimate in found] + [match(m.scene.first, m.scene.second)[1] for m in more]

@@ -62,7 +62,7 @@ def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects(
 
 
 @pytest.mark.parametrize("close", [0.05, pytest.param(0.2, marks=pytest.mark.long)])
-@pytest.mark.long_after(1)
+@pytest.mark.long
 def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one(close):
     """Merging clusters alone ends with two objects of many records in three clusters, e⁷⁰ times less probable."""
     sources, objects, _ = scene(np.random.default_rng(3), 20, 30, close, MISSED)

@@ -197,6 +197,7 @@ def test_a_course_right_at_a_berthed_ship_is_an_alarm_in_the_harbour_too():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("radar", "interval_s"), [(False, 10.0), (True, 180.0)])
+@pytest.mark.long_after(1)
 def test_a_berthed_ship_that_begins_to_move_across_the_course_is_an_alarm(radar, interval_s):
     """With AIS that still reports every three minutes, as it does below 3 kn, the radar shows that she moves."""
     own = leg((0.0, 0.0), (600, 0, 0), (3000, 5.0, 0))

@@ -125,6 +125,7 @@ def test_transponders_and_two_agreeing_sources_are_confirmed_at_once():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("hours", "kept_h", "same"), [(0.5, 24.0, True), (2.0, 24.0, True), (2.0, 1.5, False)])
+@pytest.mark.long_after(1)
 def test_an_identified_object_that_returns_gets_its_old_number(hours, kept_h, same):
     rng, away_s = np.random.default_rng(5), 3600.0 * hours
     early, late = np.arange(0.0, 100.0, 10.0), np.arange(away_s, away_s + 100.0, 20.0)

@@ -188,6 +188,7 @@ def test_streaks_of_one_frame_are_listed_with_their_ends_and_are_no_movers(ends,
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_comet_with_a_coma_is_one_mover():
     rate = np.array([0.9, -0.6])
 
