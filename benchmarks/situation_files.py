@@ -18,11 +18,13 @@ import numpy.typing as npt
 import pyais
 
 from benchmarks.traffic import TIME_S, Paths
-from sameas.io.sensors.format import KNOT_M_PER_S
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S
+from sameas.io.sensors.nmea import checksum
 from sameas.tracks.coordinates import FOOT_M, LocalPlane
 
 START_S, PLANE = 1_779_235_200.0, LocalPlane(54.2, 8.1)
-FEET_PER_MINUTE = FOOT_M / 60.0
+#: Seconds for which paths go on after the last report.
+AFTER_S = 6.0
 #: Seconds without an echo after which a tracker gives an object another number.
 TRACK_GAP_S = 15.0
 
@@ -35,11 +37,6 @@ class Truth:
     time_s: np.ndarray
     track: np.ndarray
     of: list[frozenset[int]]
-
-    @classmethod
-    def of_names(cls, line: np.ndarray, time_s: np.ndarray, name: Sequence[str], of: np.ndarray) -> Truth:
-        """Of reports that name the one object that they are of."""
-        return cls(line, START_S + time_s, np.array(name), [frozenset([k]) for k in of.tolist()])
 
     def of_lines(self, line: Sequence[int]) -> list[frozenset[int]]:
         """The objects of lines."""
@@ -66,15 +63,15 @@ class World:
     span_s: float
 
     @classmethod
-    def of(cls, position: npt.ArrayLike, span_s: float, *, height_m: npt.ArrayLike = 0.0,
-           length_m: npt.ArrayLike = 15.0, strength: npt.ArrayLike = 1.0) -> World:  # fmt: skip
-        """position : (n, times, 2) every second from the first of :data:`benchmarks.traffic.TIME_S`. height_m : of all,
-        (n,) of each, or (n, times)."""
+    def of(cls, position: npt.ArrayLike, *, height_m: npt.ArrayLike = 0.0, length_m: npt.ArrayLike = 15.0,
+           strength: npt.ArrayLike = 1.0) -> World:  # fmt: skip
+        """position : (n, times, 2) every second from the first of :data:`benchmarks.traffic.TIME_S` to AFTER_S after
+        the last report. height_m : of all, (n,) of each, or (n, times)."""
         places, height = np.asarray(position), np.asarray(height_m, float)
         n, times = places.shape[:2]
         height = np.broadcast_to(height[:, None] if height.ndim == 1 else height, (n, times))
         length, strong = (np.broadcast_to(np.asarray(x, float), n) for x in (length_m, strength))
-        return cls(Paths(places, np.zeros(n)), height, length, strong, span_s)
+        return cls(Paths(places, np.zeros(n)), height, length, strong, float(TIME_S[0] + times - 1 - AFTER_S))
 
     def __len__(self) -> int:
         return len(self.length_m)
@@ -111,15 +108,44 @@ class Sensor(Protocol):
         """Writes its file."""
 
 
-def _sampled(world: World, period_s: dict[int, float], misses: float, rng: np.random.Generator) -> np.ndarray:
-    """(k, 2) objects and times of reports that each sends by its period, in the order of the times."""
-    rows = []
-    for k, period in period_s.items():
-        times = np.arange(rng.uniform(0.0, period), world.span_s, period) + rng.uniform(-0.05, 0.05)
-        times = np.maximum(times[rng.random(len(times)) >= misses], 0.0)
-        rows.append(np.column_stack([np.full(len(times), k), times]))
-    out = np.concatenate(rows)
-    return out[np.argsort(out[:, 1], kind="stable")]
+@dataclass(frozen=True)
+class Sent:
+    """What objects send of themselves, (k,) reports in the order of their times: objects, times, places, velocities."""
+
+    of: np.ndarray
+    time_s: np.ndarray
+    place: np.ndarray
+    velocity: np.ndarray
+
+    @classmethod
+    def by(cls, world: World, period_s: dict[int, float], misses: float, rng: np.random.Generator) -> Sent:
+        """Of each object by its period."""
+        rows = []
+        for k, period in period_s.items():
+            times = np.arange(rng.uniform(0.0, period), world.span_s, period) + rng.uniform(-0.05, 0.05)
+            times = np.maximum(times[rng.random(len(times)) >= misses], 0.0)
+            rows.append(np.column_stack([np.full(len(times), k), times]))
+        out = np.concatenate(rows)
+        of, time_s = out[np.argsort(out[:, 1], kind="stable")].T
+        of = of.astype(int)
+        return cls(of, time_s, *world.paths.at(of, time_s))
+
+    def __len__(self) -> int:
+        return len(self.of)
+
+    @property
+    def course_deg(self) -> np.ndarray:
+        """(k,) courses."""
+        return np.degrees(np.arctan2(*self.velocity.T)) % 360.0
+
+    def fixes(self, sigma_m: float, rng: np.random.Generator, antenna_m: np.ndarray | float = 0.0) -> np.ndarray:
+        """(2, k) latitudes and longitudes as measured. antenna_m : (k, 2) from the middle of the object."""
+        return np.array(PLANE.to_geodetic(self.place + antenna_m + sigma_m * rng.normal(size=self.place.shape)))
+
+    def truth(self, line: np.ndarray, names: Callable[[int], str]) -> Truth:
+        """What the reports in these lines are of. names : the track of each object."""
+        of = self.of.tolist()
+        return Truth(line, START_S + self.time_s, np.array(list(map(names, of))), [frozenset([k]) for k in of])
 
 
 @dataclass(frozen=True)
@@ -142,31 +168,26 @@ class Ais:
         return 'kind = "ais"'
 
     def write(self, path: Path, world: World, rng: np.random.Generator) -> Truth:
-        of, time_s = _sampled(world, self.period_s, self.misses, rng).T
-        of = of.astype(int)
-        place, velocity = world.paths.at(of, time_s)
-        ahead = world.directions(of, time_s)
-        antenna = (rng.uniform(-0.3, 0.3, len(world)) * world.length_m)[of, None] * ahead
-        lat, lon = PLANE.to_geodetic(place + antenna + self.sigma_m * rng.normal(size=place.shape))
-        speed = np.abs(np.hypot(*velocity.T) / KNOT_M_PER_S + 0.1 * rng.normal(size=len(of)))
-        course = (np.degrees(np.arctan2(*velocity.T)) + 2.0 * rng.normal(size=len(of))) % 360.0
+        sent = Sent.by(world, self.period_s, self.misses, rng)
+        ahead = world.directions(sent.of, sent.time_s)
+        antenna = (rng.uniform(-0.3, 0.3, len(world)) * world.length_m)[sent.of, None] * ahead
+        lat, lon = sent.fixes(self.sigma_m, rng, antenna)
+        speed = np.abs(np.hypot(*sent.velocity.T) / KNOT_M_PER_S + 0.1 * rng.normal(size=len(sent)))
+        course = (sent.course_deg + 2.0 * rng.normal(size=len(sent))) % 360.0
         # Of class A, the compass; of all, whether the receiver is corrected.
         heading, accurate = np.degrees(np.arctan2(*ahead.T)) % 360.0, rng.random(len(world)) < 0.5
         lines = []
-        for k, one in enumerate(of.tolist()):
+        for k, (one, t) in enumerate(zip(sent.of.tolist(), sent.time_s.tolist(), strict=True)):
             message = {"type": 18 if one in self.class_b else 1, "mmsi": 211000001 + one, "lat": lat[k], "lon": lon[k],
-                       "speed": round(speed[k], 1), "course": round(course[k], 1), "second": int(time_s[k]) % 60,
+                       "speed": round(speed[k], 1), "course": round(course[k], 1), "second": int(t) % 60,
                        "accuracy": bool(accurate[one]), "heading": 511}  # fmt: skip
             if one not in self.class_b:
                 message |= {"status": 5 if one in self.moored else 0, "heading": int(heading[k])}
             [sentence] = pyais.encode_dict(message, talker_id="AI", sentence_type="VDM")
-            tag = f"c:{int(START_S + time_s[k] + 0.3)}"
-            check = 0
-            for letter in tag.encode():
-                check ^= letter
-            lines.append(f"\\{tag}*{check:02X}\\{sentence}")
+            tag = f"c:{int(START_S + t + 0.3)}"
+            lines.append(f"\\{tag}*{checksum(tag):02X}\\{sentence}")
         path.write_text("\n".join(lines) + "\n")
-        return Truth.of_names(1 + np.arange(len(of)), time_s, [str(211000001 + k) for k in of.tolist()], of)
+        return sent.truth(1 + np.arange(len(sent)), lambda k: str(211000001 + k))
 
 
 @dataclass(frozen=True)
@@ -185,22 +206,20 @@ class AdsB:
         return 'kind = "ads-b"'
 
     def write(self, path: Path, world: World, rng: np.random.Generator) -> Truth:
-        of, time_s = _sampled(world, dict.fromkeys(self.which, 1.0), self.misses, rng).T
-        of = of.astype(int)
-        place, velocity = world.paths.at(of, time_s)
-        lat, lon = PLANE.to_geodetic(place + self.sigma_m * rng.normal(size=place.shape))
-        height, climb = world.heights(of, time_s)
+        sent = Sent.by(world, dict.fromkeys(self.which, 1.0), self.misses, rng)
+        lat, lon = sent.fixes(self.sigma_m, rng)
+        height, climb = world.heights(sent.of, sent.time_s)
         feet = 25.0 * np.round((height + self.pressure_offset_m) / FOOT_M / 25.0)
-        speed = np.hypot(*(velocity + 0.5 * rng.normal(size=velocity.shape)).T) / KNOT_M_PER_S
-        course = np.degrees(np.arctan2(*velocity.T)) % 360.0
-        lines = []
-        for k, one in enumerate(of.tolist()):
-            when = datetime.fromtimestamp(START_S + time_s[k] + 0.1, UTC).strftime("%Y/%m/%d,%H:%M:%S.%f")[:-3]
+        speed = np.hypot(*(sent.velocity + 0.5 * rng.normal(size=sent.velocity.shape)).T) / KNOT_M_PER_S
+        course, lines = sent.course_deg, []
+        for k, (one, t) in enumerate(zip(sent.of.tolist(), sent.time_s.tolist(), strict=True)):
+            when = datetime.fromtimestamp(START_S + t + 0.1, UTC).strftime("%Y/%m/%d,%H:%M:%S.%f")[:-3]
             head = f"1,1,{0x3C6500 + one:06X},1,{when},{when}"
-            lines.append(f"MSG,4,{head},,,{speed[k]:.0f},{course[k]:.0f},,,{climb[k] / FEET_PER_MINUTE:.0f},,,,,0")
+            rate = climb[k] / FEET_PER_MINUTE_M_PER_S
+            lines.append(f"MSG,4,{head},,,{speed[k]:.0f},{course[k]:.0f},,,{rate:.0f},,,,,0")
             lines.append(f"MSG,3,{head},,{feet[k]:.0f},,,{lat[k]:.5f},{lon[k]:.5f},,,0,0,0,0")
         path.write_text("\n".join(lines) + "\n")
-        return Truth.of_names(2 + 2 * np.arange(len(of)), time_s, [f"{0x3C6500 + k:06x}" for k in of.tolist()], of)
+        return sent.truth(2 + 2 * np.arange(len(sent)), lambda k: f"{0x3C6500 + k:06x}")
 
 
 @dataclass(frozen=True)
@@ -218,26 +237,24 @@ class Flarm:
         return ""
 
     def write(self, path: Path, world: World, rng: np.random.Generator) -> Truth:
-        of, time_s = _sampled(world, dict.fromkeys(self.which, 2.0), self.misses, rng).T
-        of = of.astype(int)
-        place, velocity = world.paths.at(of, time_s)
-        lat, lon = PLANE.to_geodetic(place + self.sigma_m * rng.normal(size=place.shape))
-        height, climb = world.heights(of, time_s)
+        sent = Sent.by(world, dict.fromkeys(self.which, 2.0), self.misses, rng)
+        lat, lon = sent.fixes(self.sigma_m, rng)
+        height, climb = world.heights(sent.of, sent.time_s)
         when = datetime.fromtimestamp(START_S, UTC)
         lines = [f"# aprsc 2.1.19 {when:%d %b %Y %H:%M:%S} GMT GLIDERN1"]
-        course, knots = np.degrees(np.arctan2(*velocity.T)) % 360.0, np.hypot(*velocity.T) / KNOT_M_PER_S
-        for k, one in enumerate(of.tolist()):
-            when = datetime.fromtimestamp(np.floor(START_S + time_s[k]), UTC)
+        course, knots = sent.course_deg, np.hypot(*sent.velocity.T) / KNOT_M_PER_S
+        for k, (one, t) in enumerate(zip(sent.of.tolist(), sent.time_s.tolist(), strict=True)):
+            when = datetime.fromtimestamp(np.floor(START_S + t), UTC)
             north, east = (np.floor(60_000.0 * degrees).astype(int) for degrees in (lat[k], lon[k]))
             places = [f"{x // 60_000:0{n}d}{x % 60_000 // 1000:02d}.{x % 1000 // 10:02d}" for x, n in
                       ((north, 2), (east, 3))]  # fmt: skip
             lines.append(
                 f"FLRDD{one:04X}>APRS,qAS,STATION:/{when:%H%M%S}h{places[0]}N/{places[1]}E'{course[k]:03.0f}/"
                 f"{knots[k]:03.0f}/A={height[k] / FOOT_M:06.0f} !W{north % 10}{east % 10}! id06DD{one:04X} "
-                f"{climb[k] / FEET_PER_MINUTE:+04.0f}fpm +0.0rot 9.5dB gps2x3"
+                f"{climb[k] / FEET_PER_MINUTE_M_PER_S:+04.0f}fpm +0.0rot 9.5dB gps2x3"
             )
         path.write_text("\n".join(lines) + "\n")
-        return Truth.of_names(2 + np.arange(len(of)), time_s, [f"dd{k:04x}" for k in of.tolist()], of)
+        return sent.truth(2 + np.arange(len(sent)), lambda k: f"dd{k:04x}")
 
 
 def everywhere(place: np.ndarray, height_m: np.ndarray) -> np.ndarray:

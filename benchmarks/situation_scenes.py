@@ -78,7 +78,7 @@ def harbour(rng: np.random.Generator) -> Built:
         paths.append(np.column_stack([east, side * -110.0 + wander(rng, t, 15.0, 60.0)]))
     silent = {int(rng.integers(moored)), moored + int(rng.integers(6))}
     period = {k: 180.0 if k < moored else 8.0 for k in range(len(paths)) if k not in silent}
-    world = World.of(paths, t[-1] - 6.0, length_m=length, strength=np.array(length) / 50.0)
+    world = World.of(paths, length_m=length, strength=np.array(length) / 50.0)
     radars = [Radar("north", (300.0, 1800.0)), Radar("south", (-900.0, -2200.0), azimuth_deg=-0.4, range_m=-15.0)]
     return world, [Ais(period, moored=frozenset(range(moored))), *radars]
 
@@ -103,7 +103,7 @@ def rescue(rng: np.random.Generator) -> Built:
         paths.append(smooth(hover + away[:, None] * [np.cos(angle), np.sin(angle)], 15.0))
         height.append(np.clip(20.0 + 0.1 * away, 20.0, 300.0))
         strength.append(2.0)
-    world = World.of(paths, t[-1] - 6.0, height_m=height, length_m=12.0, strength=strength)
+    world = World.of(paths, height_m=height, length_m=12.0, strength=strength)
     period = dict.fromkeys(boats, 10.0)
     radar = Radar("radar", (0.0, -6000.0), resolution=(35.0, 0.6), sigma_deg=0.2, misses=0.15, clutter=0.3)
     return world, [Ais(period), AdsB([6, 7]), radar]
@@ -116,7 +116,7 @@ def pilots(rng: np.random.Generator) -> Built:
     ship = np.arange(8) % 2 == 0
     length = np.where(ship, rng.uniform(90.0, 250.0, 8), 15.0)
     # The pilot boat is beside the hull, not in it.
-    world = World.of(paths.position, t[-1] - 6.0, length_m=length, strength=np.where(ship, 5.0, 1.0))
+    world = World.of(paths.position, length_m=length, strength=np.where(ship, 5.0, 1.0))
     return world, [Ais({k: 8.0 if k % 2 == 0 else 3.0 for k in range(8)}), Radar("radar", (1000.0, -4000.0))]
 
 
@@ -125,7 +125,7 @@ def tows(rng: np.random.Generator) -> Built:
     t = clock(10.0)
     paths = towed(rng, t)
     tow = np.arange(12) % 4 == 1
-    world = World.of(paths.position, t[-1] - 6.0, length_m=np.where(tow, 60.0, 25.0), strength=np.where(tow, 4.0, 1.5))
+    world = World.of(paths.position, length_m=np.where(tow, 60.0, 25.0), strength=np.where(tow, 4.0, 1.5))
     stated = "errors = { range_m = 80, bearing_deg = 2.0 }"
     radars = [Radar("west", (-2000.0, 0.0), sigma_m=6.0, described=stated),
               Radar("east", (3500.0, -500.0), sigma_m=6.0, azimuth_deg=-0.2, described=stated)]  # fmt: skip
@@ -143,7 +143,7 @@ def convoy(rng: np.random.Generator) -> Built:
         ahead = -rng.uniform(320.0, 520.0) * (k // 2) - 100.0 * (k % 2)
         aside = (k % 2 - 0.5) * rng.uniform(300.0, 600.0)
         paths.append(abreast(guide, ahead + wander(rng, t, 20.0, 120.0), aside + wander(rng, t, 20.0, 120.0)))
-    world = World.of(paths, t[-1] - 6.0, length_m=rng.uniform(80.0, 180.0, 8), strength=4.0)
+    world = World.of(paths, length_m=rng.uniform(80.0, 180.0, 8), strength=4.0)
     named = rng.permutation(8)[:4].tolist()
     radars = [Radar("flag", (1500.0, -7000.0)), Radar("coast", (-9000.0, 4000.0), azimuth_deg=-0.5)]
     return world, [Ais(dict.fromkeys(named, 6.0)), *radars]
@@ -156,7 +156,7 @@ def regatta(rng: np.random.Generator) -> Built:
         tack = np.sign(np.sin(2.0 * np.pi * (t + rng.uniform(0.0, 60.0)) / rng.uniform(110.0, 170.0)))
         heading = np.pi / 2.0 + tack * np.radians(42.0) + wander(rng, t, 0.05, 20.0)
         paths.append(smooth(along(heading, 2.6 + 0.15 * rng.normal(), rng.uniform(-75.0, 75.0, 2)), 5.0))
-    world = World.of(paths, t[-1] - 6.0, length_m=10.0)
+    world = World.of(paths, length_m=10.0)
     named = np.flatnonzero(rng.random(25) < 0.8).tolist()
     ais = Ais(dict.fromkeys(named, 30.0), class_b=frozenset(named))
     return world, [ais, Radar("radar", (1800.0, 0.0), resolution=(25.0, 0.8), sigma_m=6.0)]
@@ -174,7 +174,7 @@ def oil_rig(rng: np.random.Generator) -> Built:
         angle = np.where(t < 0.5 * (lands + leaves), rng.uniform(2.0, 3.5), rng.uniform(2.0, 3.5))
         paths.append(smooth(away[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1), 12.0))
         height.append(np.clip(40.0 + 0.06 * away, 40.0, 600.0))
-    world = World.of(paths, t[-1] - 6.0, height_m=height, length_m=[90.0, 80.0, 80.0, *[15.0] * 5],
+    world = World.of(paths, height_m=height, length_m=[90.0, 80.0, 80.0, *[15.0] * 5],
                      strength=[20.0, 6.0, 6.0, *[1.0] * 5])  # fmt: skip
     radar = replace(AIR, site=(-45e3, 20e3), period_s=5.0, sees=lambda place, height_m: height_m > 100.0)
     return world, [Ais({0: 180.0, 1: 180.0, 2: 8.0}, moored=frozenset([0])), AdsB(range(3, 8)), radar]
@@ -191,7 +191,7 @@ def jets(rng: np.random.Generator) -> Built:
         aside = rng.uniform(150.0, 600.0) + wander(rng, t, 50.0, 60.0)
         paths += [lead, abreast(lead, -0.5 * aside, aside)]
         height += [3000.0 + 700.0 * k + 0.0 * t, 3000.0 + 700.0 * k + 20.0 + 0.0 * t]
-    world = World.of(paths, t[-1] - 6.0, height_m=height)
+    world = World.of(paths, height_m=height)
     return world, [AdsB(range(0, 8, 2)), replace(AIR, site=(5e3, -30e3), period_s=5.0, heights=0.7)]
 
 
@@ -204,7 +204,7 @@ def thermal(rng: np.random.Generator) -> Built:
         angle = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(speed / radius)
         paths.append(centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1))
         height.append(rng.uniform(600.0, 1600.0) + np.cumsum(1.5 + wander(rng, t, 0.8, 60.0)))
-    world = World.of(paths, t[-1] - 6.0, height_m=height)
+    world = World.of(paths, height_m=height)
     order = rng.permutation(14)
     return world, [AdsB(sorted(order[:8].tolist())), Flarm(sorted(order[3:].tolist()))]
 
@@ -219,7 +219,7 @@ def holding(rng: np.random.Generator) -> Built:
         path = along(np.cumsum(rate), rng.uniform(105.0, 120.0), [0.0, 0.0])
         path += rng.normal(0.0, 300.0, 2) - path.mean(axis=0) - np.outer(t, np.polyfit(t, path, 1)[0])
         paths.append(path)
-    world = World.of(paths, t[-1] - 6.0, height_m=2400.0 + 300.0 * np.arange(5))
+    world = World.of(paths, height_m=2400.0 + 300.0 * np.arange(5))
     radars = [replace(AIR, name="approach", site=(-20e3, 5e3), period_s=4.0, numbers=False, clutter=1.0),
               replace(AIR, name="route", site=(40e3, -45e3), period_s=8.0, numbers=False, clutter=1.0)]  # fmt: skip
     return world, radars
@@ -236,7 +236,7 @@ def approach(rng: np.random.Generator) -> Built:
         path = np.column_stack([to_go - bend + bend * np.cos(angle), 900.0 * side + bend * np.sin(angle)])
         paths.append(smooth(path + rng.normal(0.0, 40.0, 2), 10.0))
         height.append(np.clip(0.052 * to_go, 100.0, 2500.0) + 300.0 * (k % 2))
-    world = World.of(paths, t[-1] - 6.0, height_m=height)
+    world = World.of(paths, height_m=height)
     named = sorted(rng.permutation(9)[:7].tolist())
     radar = replace(AIR, site=(3e3, -2e3), period_s=4.0, numbers=False, heights=0.5, clutter=1.0)
     return world, [AdsB(named), radar]
@@ -259,7 +259,7 @@ def wind_farm(rng: np.random.Generator) -> Built:
             berth, at_s = there, len(way)
         paths.append(smooth(way[: len(t)], 6.0))
     strength = [6.0] * 16 + [1.5] * 4
-    world = World.of(paths, t[-1] - 6.0, length_m=[8.0] * 16 + [25.0] * 4, strength=strength)
+    world = World.of(paths, length_m=[8.0] * 16 + [25.0] * 4, strength=strength)
     boats = list(range(16, 20))
     ais = Ais(dict.fromkeys(boats, 30.0), class_b=frozenset(boats))
     return world, [ais, Radar("radar", (-3500.0, 900.0), resolution=(30.0, 0.7))]
@@ -281,7 +281,7 @@ def river(rng: np.random.Generator) -> Built:
         x = side * np.cumsum(speed / np.sqrt(1.0 + slope**2)) + x[0]
         centre = np.column_stack([x, 500.0 * np.sin(x / 600.0)])
         paths.append(abreast(smooth(centre), 0.0, np.full(len(t), -20.0) + wander(rng, t, 3.0, 60.0)))
-    world = World.of(paths, t[-1] - 6.0, length_m=rng.uniform(60.0, 130.0, 12), strength=3.0)
+    world = World.of(paths, length_m=rng.uniform(60.0, 130.0, 12), strength=3.0)
     silent = int(rng.integers(12))
     radar = Radar("radar", (0.0, 700.0), sees=lambda place, _: np.abs(place[:, 0]) < 900.0, resolution=(20.0, 1.0))
     return world, [Ais({k: 8.0 for k in range(12) if k != silent}), radar]

@@ -63,11 +63,15 @@ def _in_plain_words(parameter: Any) -> Any:
     return parameter
 
 
-class _Group(TyperGroup):
-    """All commands."""
+class _InPlainWords:
+    """Part of a command or a group: the parameters in plain words."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return [_in_plain_words(one) for one in super().get_params(ctx)]
+        return [_in_plain_words(one) for one in super().get_params(ctx)]  # type: ignore[misc]
+
+
+class _Group(_InPlainWords, TyperGroup):
+    """All commands."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)
@@ -103,11 +107,8 @@ COMMANDS = {
 _WITH_ERRORS = {"match", "many", "internal"}
 
 
-class _Recorded(TyperCommand):
+class _Recorded(_InPlainWords, TyperCommand):
     """A command that records its arguments as typed, for provenance."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        return [_in_plain_words(one) for one in super().get_params(ctx)]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)

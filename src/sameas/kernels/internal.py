@@ -184,30 +184,19 @@ def _divided(rows: RowArrays, log_density: float, model: RowModel, of_row: IntAr
     o = 0
     while o < count:
         members = _members(of_row, o)
-        gain, second = _best_division(members, rows, log_density, model)
-        if gain > LEAST_GAIN:
+        if len(members) < 2:
+            o += 1
+            continue
+        sides, gains = _divisions(members, rows, log_density, model)
+        best = np.argmax(gains)
+        if gains[best] > LEAST_GAIN:
             for m in range(len(members)):
-                if second[m]:
+                if sides[best, m]:
                     of_row[members[m]] = count
             count += 1
         else:
             o += 1
     return count
-
-
-@part
-def _best_division(members: IntArray, rows: RowArrays, log_density: float, model: RowModel) -> tuple[float, BoolArray]:
-    """The gain of the best division found of an object, and (k,) its rows in the second part."""
-    k = len(members)
-    best, second = NEGLIGIBLE, np.zeros(k, np.bool_)
-    if k < 2:
-        return best, second
-    sides, gains = _divisions(members, rows, log_density, model)
-    for start in range(len(gains)):
-        if gains[start] > best:
-            best = gains[start]
-            second[:] = sides[start]
-    return best, second
 
 
 @part
@@ -249,8 +238,9 @@ def _divisions(members: IntArray, rows: RowArrays, log_density: float, model: Ro
 
 
 @part
-def _odds_of_two(members: IntArray, rows: RowArrays, log_density: float, model: RowModel) -> float:
-    """The sum of the weights of all divisions of an object, over its weight: those into halves and near to these.
+def _odds_of_two(members: IntArray, rows: RowArrays, log_density: float, model: RowModel) -> tuple[float, int]:
+    """The sum of the weights of all divisions of an object, over its weight: those into halves and near to these; and
+    the number of rows of a part of the best one.
 
     Two near objects have thousands of divisions, of which none weighs much: of eight rows each 2σ apart the best has a
     tenth of the sum. Single rows are moved by themselves, and left out here.
@@ -258,7 +248,7 @@ def _odds_of_two(members: IntArray, rows: RowArrays, log_density: float, model: 
     k = len(members)
     total = 0.0
     if k < 4:
-        return total
+        return total, 0
     sides, gains = _divisions(members, rows, log_density, model)
     for start in range(2):
         number = np.count_nonzero(sides[start])
@@ -267,7 +257,7 @@ def _odds_of_two(members: IntArray, rows: RowArrays, log_density: float, model: 
             continue
         log_ways = _log_ways(members, sides[start], rows, log_density, model)
         total += math.exp(min(gains[start] + log_ways, -NEGLIGIBLE))
-    return total
+    return total, np.count_nonzero(sides[np.argmax(gains)])
 
 
 @part
@@ -542,8 +532,8 @@ def _probabilities(
         weights[o] = _log_weight(_members(of_row, o), rows, log_density, model, trial)
     for o in range(count):
         own = _members(of_row, o)
-        second = _best_division(own, rows, log_density, model)[1]
-        division, best_union, with_rows = _odds_of_two(own, rows, log_density, model), 0.0, 0
+        division, second_rows = _odds_of_two(own, rows, log_density, model)
+        best_union, with_rows = 0.0, 0
         whole = 1.0 / max(exact[o], LEAST_P) + division
         for other in range(count):
             if other == o:
@@ -553,7 +543,7 @@ def _probabilities(
             whole += union
             if union > best_union:
                 best_union, with_rows = union, sizes[other]
-        alternative[own[0], 0], alternative[own[0], 1] = division / whole, np.count_nonzero(second)
+        alternative[own[0], 0], alternative[own[0], 1] = division / whole, second_rows
         alternative[own[0], 2], alternative[own[0], 3] = best_union / whole, with_rows
         for i in own:
             p_object[i] = 1.0 / whole

@@ -25,6 +25,7 @@ import numpy as np
 from sameas.errors import InputError, blanked, reading
 from sameas.io.sensors.asterix_tracks import SentTracks, track_blocks
 from sameas.io.sensors.format import KNOT_M_PER_S
+from sameas.io.sensors.nmea import checksum
 from sameas.io.sensors.signalk import FUSED
 from sameas.live.situation import Situation
 from sameas.tracks.coordinates import MILE_M
@@ -145,10 +146,7 @@ def sentence(body: str) -> bytes:
     >>> sentence("HEHDT,90.0,T")
     b'$HEHDT,90.0,T*16\\r\\n'
     """
-    checksum = 0
-    for letter in body.encode("ascii"):
-        checksum ^= letter
-    return f"${body}*{checksum:02X}\r\n".encode("ascii")
+    return f"${body}*{checksum(body):02X}\r\n".encode("ascii")
 
 
 def cot(situation: Situation) -> Iterator[bytes]:

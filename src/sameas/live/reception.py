@@ -81,10 +81,11 @@ class SourceState:
         if stamp_s != self.stamp_s:
             self.stamp_s, self.moved_s = stamp_s, received_s
         self.delay_s = received_s - stamp_s
-        if 0.0 < received_s - self.last_s < math.inf:
-            self.pauses_s.append(received_s - self.last_s)
-        if RESUMED_S < received_s - self.last_s < math.inf:
-            self.pause_s, self.resumed_s = received_s - self.last_s, received_s
+        pause_s = received_s - self.last_s
+        if 0.0 < pause_s < math.inf:
+            self.pauses_s.append(pause_s)
+            if pause_s > RESUMED_S:
+                self.pause_s, self.resumed_s = pause_s, received_s
 
     def clock_words(self, now_s: float) -> str:
         """What makes the time stamps differ from the times of receipt: their source repeats its last reports, sends
@@ -213,12 +214,11 @@ class Reception:
         for name, state in self.sources.items() if self.replay is None else ():
             if name in on_silent:
                 continue
-            never = not math.isfinite(state.last_s)
+            never, allowed_s = not math.isfinite(state.last_s), self._allowed_s(name)
             if never and (reason := self._misfit(name)):
                 out.append(Alarm(f"silent {name}", "source", f"{name}: none of its data can be used: {reason}"))
-            elif clock_s - max(state.last_s, self.began_s) > self._allowed_s(name) and name not in excused:
-                since = self._since(state.last_s, self._allowed_s(name))
-                text = f"{name} has sent no report {since}: {self._silence(name)}"
+            elif clock_s - max(state.last_s, self.began_s) > allowed_s and name not in excused:
+                text = f"{name} has sent no report {_since(state.last_s, allowed_s)}: {self._silence(name)}"
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 words = state.clock_words(clock_s)
@@ -247,7 +247,7 @@ class Reception:
     def _wire_alarm(self, url: str, names: Sequence[str]) -> Alarm:
         """The alarm of a silent wire of several sources, one for all: their silence has one cause."""
         state = self.wires[url].state
-        since = self._since(state.last_s, self.settings.watch.silent_s)
+        since = _since(state.last_s, self.settings.watch.silent_s)
         why = "nothing has arrived" if state.connected else f"it is not connected ({state.error or 'no answer'})"
         return Alarm(f"silent {url}", "source", f"{url}, of {listed(names)}, is silent {since}: {why}")
 
@@ -256,11 +256,6 @@ class Reception:
         state, kind = self.sources[name], self.settings.sources[name].description.kind
         usual_s = state.longest_pause_s(kind) if math.isfinite(state.last_s) else 0.0
         return max(self.settings.watch.silent_s, usual_s)
-
-    @staticmethod
-    def _since(last_s: float, silent_s: float) -> str:
-        """For how long something is silent whose last sign was at ``last_s``, −∞ for none, in words."""
-        return f"for {silent_s:.0f} s" if math.isfinite(last_s) else "since the watch began"
 
     def _zone_hint(self, name: str) -> str:
         """The remedy for a clock that is wrong by whole hours, where its format can have any zone."""
@@ -365,3 +360,8 @@ def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
                 recorder = Recorder(Path(watch.record), recorded, watch.record_hours * 3600.0)
             wires[source.url] = Wire(source.url, stream, clock=clock, recorder=recorder, login=source.login)
     return wires
+
+
+def _since(last_s: float, silent_s: float) -> str:
+    """For how long something is silent whose last sign was at ``last_s``, −∞ for none, in words."""
+    return f"for {silent_s:.0f} s" if math.isfinite(last_s) else "since the watch began"

@@ -113,9 +113,8 @@ class Situation:
         others = np.ones(len(shown), bool)
         for name in self.of_aircraft:
             others &= source != name
-        height = np.ma.filled(objects.get("height_m", np.full(len(number), np.nan)), np.nan)
         flies = (objects["icao"] != "") | np.char.startswith(objects["mmsi"].astype(str), RESCUE)
-        flies |= np.nan_to_num(height) > FLYING_M
+        flies |= np.nan_to_num(self._heights[0]) > FLYING_M
         flies |= np.isin(number, shown) & ~np.isin(number, shown[others])
         return frozenset(number[flies].tolist())
 
@@ -146,29 +145,34 @@ class Situation:
             _numbers(o["vy_m_per_s"], 2), _numbers(o["speed_m_per_s"], 2), _numbers(o["course_deg"], 1),
             _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), o["n_sources"].tolist(),
             _numbers(o["probability"], 5), o["ambiguous"].astype(int).tolist(), _numbers(o["p_runner_up"], 5),
-            *(_numbers(values, 1) for values in (*self._heights(), o.get("climb_m_per_s", unknown))),
+            *(_numbers(values, 1) for values in (*self._shown_heights(), o.get("climb_m_per_s", unknown))),
             *(o[name].tolist() for name in OBJECT[OBJECT.index("label") :]),
         ]  # fmt: skip
         rows: list[tuple[Any, ...]] = list(zip(*columns, strict=True))
         return {int(row[0]): row for row in rows}
 
+    @cached_property
     def _heights(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) heights of the objects and their 1σ, as a page shows them: of what has a transponder the heights of the
-        picture, as flight levels are; of others those above the ellipsoid."""
-        o = self.objects
-        if "height_m" not in o:
-            return np.full(len(o["object"]), np.nan), np.full(len(o["object"]), np.nan)
-        height, sigma = (np.ma.filled(o[name], np.nan) for name in ("height_m", "sigma_height_m"))
-        if self.heights is None:
-            return height, sigma
-        has_level = (o["icao"] != "") | (o["mode_a"] != "")
-        above, sigma_above = self._above_ellipsoid(self.heights)
-        return np.where(has_level, height, above), np.where(has_level, sigma, sigma_above)
+        """(n,) heights of the objects and their 1σ, NaN where unknown."""
+        unknown = np.full(len(self.objects["object"]), np.nan)
+        height, sigma = (
+            np.ma.filled(self.objects.get(name, unknown), np.nan) for name in ("height_m", "sigma_height_m")
+        )
+        return height, sigma
 
-    def _above_ellipsoid(self, heights: HeightModel) -> tuple[FloatArray, FloatArray]:
-        """(n,) heights of the objects above the ellipsoid and their 1σ."""
-        height, sigma = (np.ma.filled(self.objects[name], np.nan) for name in ("height_m", "sigma_height_m"))
-        return heights.above_ellipsoid(height, sigma)
+    @cached_property
+    def _above_ellipsoid(self) -> tuple[FloatArray, FloatArray] | None:
+        """(n,) the same above the ellipsoid; None where no source reports heights."""
+        return None if self.heights is None else self.heights.above_ellipsoid(*self._heights)
+
+    def _shown_heights(self) -> list[FloatArray]:
+        """(n,) the heights that a page shows and their 1σ: of what has a transponder those of the picture, as flight
+        levels are; of others those above the ellipsoid."""
+        if self._above_ellipsoid is None:
+            return list(self._heights)
+        has_level = (self.objects["icao"] != "") | (self.objects["mode_a"] != "")
+        both = zip(self._heights, self._above_ellipsoid, strict=True)
+        return [np.where(has_level, own, above) for own, above in both]
 
     @cached_property
     def record_rows(self) -> dict[str, tuple[Any, ...]]:
@@ -192,8 +196,8 @@ class Situation:
                  if name in o]  # fmt: skip
         digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
         columns: dict[str, list[float | None]] = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
-        if self.heights is not None and "height_m" in o:
-            above = zip(("hae_m", "sigma_hae_m"), self._above_ellipsoid(self.heights), strict=True)
+        if self._above_ellipsoid is not None and "height_m" in o:
+            above = zip(("hae_m", "sigma_hae_m"), self._above_ellipsoid, strict=True)
             columns |= {name: _numbers(values, 1) for name, values in above}
         out = []
         for k, number in enumerate(o["object"].tolist()):

@@ -54,7 +54,7 @@ FALSE_POSITION_ODDS, SENSOR_SWAP, EMPTY_VOTE = 0.1, 0.01, 6.0
 #: for two minutes, and all her reports are lost then.
 SILENT_S, SILENT_ODDS = 180.0, 0.01
 #: Below this speed a ship may be one of those that report every :data:`AT_REST_EVERY_S` seconds.
-AT_REST_M_PER_S = 3.0 * MILE_M / 3600.0
+SPARSE_M_PER_S = 3.0 * MILE_M / 3600.0
 DISPLACED_S = 60.0  # a deception that begins so long before a fault of its source may be the fault's (chosen)
 SURE_DECEPTION = 0.95  # probability at which either is an alarm
 
@@ -428,7 +428,8 @@ class _TrackHistories:
             return
         longest = max(float(pauses.max()), self._longest_allowed_s(own, sightings))
         end = float(self.feeds[own.source].reports.time_s.max())
-        seen_until, within_until = (max(one.until_s(area) for one in sightings) for area in (None, self._received(own)))
+        areas = None, self.received.get(own.source)
+        seen_until, within_until = (max(one.until_s(area) for one in sightings) for area in areas)
         outside = min(within_until, end) - ended_s < SILENT_S
         last_s = min(seen_until if outside else within_until, end)
         silent_s = last_s - ended_s
@@ -457,11 +458,7 @@ class _TrackHistories:
         if self.feeds[own.source].description.kind != "ais":
             return 0.0
         slowest = min(self._mean_speed(one.track, one.rows) for one in sightings)
-        return AT_REST_EVERY_S if slowest < AT_REST_M_PER_S else 0.0
-
-    def _received(self, own: PictureTrack) -> Delaunay | None:
-        """The area within which the source of a track received reports, None where it is not known."""
-        return self.received.get(own.source)
+        return AT_REST_EVERY_S if slowest < SPARSE_M_PER_S else 0.0
 
     def _called(self, own: PictureTrack) -> str:
         """A track by the name that it last reported, where it has one, and its id."""

@@ -344,8 +344,10 @@ class NamedTracks:
             shift=taken(shift, k), motion=taken(motion, k), root_last=taken(root_last, k), root=taken(root, k),
         )  # fmt: skip
         correlation = reports.correlation_after(self.error_correlation)
-        unmodelled = reports.unmodelled_motion(old[k] + new[k])
-        old[k], drift[k] = old[k] + unmodelled, drift[k] + unmodelled
+        if reports.are_of_named_aircraft:
+            unmodelled = reports.unmodelled_motion(old[k] + new[k])
+            old[k] += unmodelled
+            drift[k] += unmodelled
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
         innovation_model(root_last, root, old, new, share, decaying, slope, noise)
@@ -434,6 +436,12 @@ class NewReports:
         """L L′ᵀ: the covariance of two reports with fully correlated errors."""
         return np.asarray(taken(self.root_last, which) @ taken(self.root, which).transpose(0, 2, 1))
 
+    @property
+    def are_of_named_aircraft(self) -> bool:
+        """Whether all sources of the scan are of aircraft that transmit their own ids."""
+        kinds = [KINDS[one.kind] for one in self.scan.now.descriptions]
+        return all(kind.self_named and kind.target == "aircraft" for kind in kinds)
+
     def unmodelled_motion(self, covariance: FloatArray) -> FloatArray:
         """(k, 2, 2) the covariance, beside that of the motion model, of the predictions of aircraft that can have moved
         so far, and moved in a way that the model excludes; 0 of all others.
@@ -441,13 +449,10 @@ class NewReports:
         covariance : (k, 2, 2) of ν, if the errors of two reports were independent.
 
         So a circling glider's prediction tells little of her place, and what is known of her and of other tracks stays:
-        begun anew every ten seconds, gliders in one thermal were paired by each instant alone. Only where all sources
-        are of aircraft that transmit their own ids: the tracks of a radar begin anew by the same motion, and what one
-        of two tracks of one object keeps would then be evidence for two.
+        begun anew every ten seconds, gliders in one thermal were paired by each instant alone. For named aircraft only:
+        the tracks of a radar begin anew by the same motion, and what one of two tracks of one object keeps would then
+        be evidence for two.
         """
-        kinds = [KINDS[one.kind] for one in self.scan.now.descriptions]
-        if not all(kind.self_named and kind.target == "aircraft" for kind in kinds):
-            return np.zeros((len(self.shift), 2, 2))
         excluded = mahalanobis_sq(self.shift, covariance) > _new_track_chi_sq()
         moved_sq = np.sum(self.shift**2, axis=1)
         excluded &= moved_sq <= (JUMP_SPEEDS * self.scan.speed_m_per_s[self.place] * self.elapsed + JUMP_M) ** 2

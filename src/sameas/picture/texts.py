@@ -32,9 +32,10 @@ def texts_of(scan: Scan) -> dict[str, NDArray[Any]]:
     What sends an id of its own, and no other name, is called by that.
     """
     out = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
-    sends = np.array([one.kind in _OWN_IDS for one in scan.now.descriptions] or [False])
-    unset = np.isin(scan.track.astype(str), ["", *UNSET["icao"]])
-    unnamed = (sends[scan.source] if len(scan) else np.zeros(0, bool)) & ~unset
+    sends = np.array([one.kind in _OWN_IDS for one in scan.now.descriptions], bool)
+    if not sends.any():
+        return out
+    unnamed = sends[scan.source] & ~np.isin(scan.track.astype(str), ["", *UNSET["icao"]])
     for name in NAMES:
         unnamed &= out[name] == "" if name in out else True
     if unnamed.any():

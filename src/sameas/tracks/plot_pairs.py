@@ -179,11 +179,10 @@ class Blocks:
 
     @classmethod
     def of(cls, plots: Plots) -> Blocks:
-        blocks = np.array_split(np.arange(len(plots)), max(min(BLOCKS, len(plots)), 1))
-        first, last = (np.array([block[end] for block in blocks if len(block)], np.int64) for end in (0, -1))
-        moved_m = [np.hypot(*np.ptp(plots.sensor[block], axis=0)) for block in blocks if len(block)]
-        span_s = plots.time_s[last] - plots.time_s[first]
-        return cls(plots, last - first + 1, first, span_s, np.array(moved_m))
+        bounds = np.linspace(0, len(plots), min(BLOCKS, len(plots)) + 1).astype(np.int64)
+        first, last = bounds[:-1], bounds[1:] - 1
+        moved = np.maximum.reduceat(plots.sensor, first) - np.minimum.reduceat(plots.sensor, first)
+        return cls(plots, np.diff(bounds), first, plots.time_s[last] - plots.time_s[first], np.hypot(*moved.T))
 
     def within(self, reach_m: float, path: Path) -> IntArray:
         """The plots at whose times a track may be within reach of the sensor."""
